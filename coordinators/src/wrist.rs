@@ -1,7 +1,11 @@
 //! The camera on a hand: by how much the gripper is beside what it is to grip (SORMA technical report, section 2.1.4: preshape
 //! position by vision). The Service DiskFind answers that, and learns it from four examples.
 
-use ctos::task::Context;
+use ctos::{
+    config::{App, TaskConfig},
+    diagnostic::{Finding, Findings},
+    task::Context,
+};
 use serde::Deserialize;
 use vss::command::{DiskOffset, DiskReport, VisionError};
 
@@ -20,7 +24,7 @@ pub struct WristArgs {
     camera: String,
     /// The Services Manager of VSS.
     #[serde(default = "vsm_task")]
-    pub vsm: String,
+    vsm: String,
     /// Half the side of the square whose corners are the examples, m.
     #[serde(default = "half_m")]
     pub half_m: f64,
@@ -42,21 +46,28 @@ fn most_m() -> f64 {
 }
 
 impl WristArgs {
-    /// Whether they make sense.
-    ///
-    /// # Errors
-    /// A key, and what is wrong with it.
-    pub fn check(&self) -> Result<(), (&'static str, String)> {
-        for (key, value) in [("wrist.half_m", self.half_m), ("wrist.most_m", self.most_m)] {
+    /// Findings where they make no sense; `key` is theirs among the arguments of the task.
+    pub fn check(
+        &self,
+        task: &TaskConfig,
+        app: &App,
+        key: &str,
+        code: &'static str,
+        findings: &mut Findings,
+    ) {
+        crate::need_task(task, app, &format!("{key}.vsm"), &self.vsm, findings);
+        for (part, value) in [("half_m", self.half_m), ("most_m", self.most_m)] {
             if !(1e-3..=0.1).contains(&value) {
-                return Err((key, format!("`{key}` is {value}; give from 0.001 to 0.1 m")));
+                let key = format!("{key}.{part}");
+                let place = task.args.locate(&key).unwrap_or_else(|| task.place.clone());
+                let text = format!("`{key}` is {value}; give from 0.001 to 0.1 m");
+                findings.push(Finding::error(code, text).at(place));
             }
         }
-        Ok(())
     }
 
-    /// How far it is to where the gripper grips the thing, along the axes of the tool, m, from where it was thought to be; the
-    /// gripper stands so far `beside` that. `None` as long as four examples are not learned.
+    /// How far the thing is from where it was thought to be, m, along the axes of the tool. The gripper looks from `beside` that
+    /// place, m. `None` as long as four examples are not learned.
     ///
     /// # Errors
     /// It is not seen, or not where it can be.
@@ -70,10 +81,8 @@ impl WristArgs {
             Err(error) if error.outcome == vss::command::Outcome::Refused => return Ok(None),
             Err(error) => return Err(unseen(&error.reason)),
         };
-        let told = report.disk.correction.filter(|found| found.good);
-        let told = told.ok_or_else(|| {
-            unseen("what the camera on the hand sees does not look like what it has learned")
-        })?;
+        let none = || unseen("the camera on the hand tells no correction");
+        let told = report.disk.correction.ok_or_else(none)?;
         let shift = [beside[0] + told.by[0], beside[1] + told.by[1]];
         let off_m = shift[0].hypot(shift[1]);
         if off_m > self.most_m {
@@ -90,8 +99,15 @@ impl WristArgs {
         Ok(Some(shift))
     }
 
-    /// Shows the camera the thing from four places, and goes back: `go` has the gripper stand so far, m, from where it grips the
-    /// thing, along the axes of the tool. What the camera does not see teaches nothing.
+    /// Where the gripper stands for the examples, m, along the axes of the tool from where it grips the thing.
+    #[must_use]
+    pub fn corners(&self) -> [[f64; 2]; 4] {
+        let half = self.half_m;
+        [[-half, -half], [half, -half], [-half, half], [half, half]]
+    }
+
+    /// Shows the camera the thing from the [corners](Self::corners), to which `go` brings the gripper, and goes back. What the camera
+    /// does not see teaches nothing.
     ///
     /// # Errors
     /// Those of `go`.
@@ -100,8 +116,7 @@ impl WristArgs {
         cx: &Context,
         go: impl AsyncFn([f64; 2]) -> Result<(), Failure>,
     ) -> Result<(), Failure> {
-        let half = self.half_m;
-        for corner in [[-half, -half], [half, -half], [-half, half], [half, half]] {
+        for corner in self.corners() {
             go(corner).await?;
             if let Err(error) = self.look(cx, Some(corner)).await {
                 tracing::warn!(%error, "the camera on the hand learns nothing here");

@@ -307,7 +307,8 @@ fn drawn(disk: &DiskSight) -> Drawing {
     });
     let (colour, said) = match disk.correction {
         Some(Correction { by, .. }) => {
-            let [x, y] = by.map(|along| along * 1e3);
+            // No zero has a sign.
+            let [x, y] = by.map(|along| (along * 1e4).round() / 10.0 + 0.0);
             (CORRECTED, format!("move by {x:.1}, {y:.1} mm"))
         }
         None => (TAUGHT, format!("example {} of {EXAMPLES}", disk.examples)),

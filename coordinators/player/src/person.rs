@@ -5,7 +5,7 @@ use checkers::{Colour, Limits, Move, Numbering, Position, Variant, each, pdn, se
 use rand::RngExt;
 
 use crate::{
-    play::STRAIGHT,
+    play::{ALL_STRAIGHT, STRAIGHT},
     player::recorded,
     table::Table,
     wire::{Hue, centre},
@@ -132,6 +132,8 @@ impl Person {
             if !matches!(self.at, At::Moves(..)) {
                 self.reach(table, now, Deed::Straighten(squares.collect()));
             }
+        } else if words.contains(ALL_STRAIGHT) && !matches!(self.at, At::Moves(..)) {
+            self.reach(table, now, Deed::Straighten((0..32).collect()));
         } else if words.contains("not accepted") || words.contains("not as it should be") {
             self.repair(table, words, now);
         }
@@ -468,7 +470,11 @@ pub fn count(table: &mut Table) {
 
 #[cfg(test)]
 mod tests {
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+
     use super::*;
+    use crate::table::{Chances, Stack};
 
     fn position(fen: &str) -> Position {
         Position::read(fen, Variant::Brazilian, Numbering::Plain).unwrap()
@@ -499,5 +505,22 @@ mod tests {
             Numbering::Plain,
         );
         assert_eq!(after, position("W:W17:B6,K9"));
+    }
+
+    #[test]
+    fn a_disc_that_people_are_asked_for_lies_elsewhere_or_else_on_no_square() {
+        let rng = ChaCha8Rng::seed_from_u64(1);
+        let mut table = Table::new(Chances::default(), Position::start(Colour::White), rng);
+        table.away = vec![Hue::Light];
+        assert!(table.take_stray(Hue::Light));
+        assert!(table.away.is_empty());
+        assert!(!table.take_stray(Hue::Light), "all stand on squares");
+        table.stacks.push(Stack {
+            on_board: true,
+            at: [0.0; 2],
+            discs: vec![Hue::Light],
+        });
+        assert!(!table.take_stray(Hue::Dark));
+        assert!(table.take_stray(Hue::Light) && !table.take_stray(Hue::Light));
     }
 }

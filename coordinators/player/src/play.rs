@@ -23,6 +23,7 @@ pub(crate) const POWER: &str = "please switch it on";
 pub(crate) const MOVE_FOR_ME: &str = "please make my move";
 pub(crate) const CROWN: &str = "please stack the crown";
 pub(crate) const STRAIGHT: &str = "put it in the middle of ";
+pub(crate) const ALL_STRAIGHT: &str = "put each in the middle of its square";
 
 /// A game, its state, and how it is watched.
 pub struct Play {
@@ -153,7 +154,7 @@ impl Play {
     pub fn again(&mut self) {
         let new = Self::new(self.game.variant(), self.start, self.ours);
         let before = std::mem::replace(&mut self.state, new.state);
-        (self.game, self.watch) = (new.game, new.watch);
+        (self.game, self.watch, self.beyond) = (new.game, new.watch, new.beyond);
         self.state.errand.number = before.errand.number;
         (self.state.said, self.state.wish) = (before.said, before.wish);
     }

@@ -4,7 +4,7 @@
 mod ahead;
 mod sight;
 
-use std::time::Duration;
+use std::{cell::Cell, time::Duration};
 
 use coordinators::{
     arm::{self, Arm, ArmKeys},
@@ -13,7 +13,7 @@ use coordinators::{
 };
 use ctos::{
     config::{App, TaskConfig},
-    diagnostic::{Finding, Findings},
+    diagnostic::Findings,
     message::Command,
     task::{Context, HandlerError},
 };
@@ -22,7 +22,10 @@ use mcs_hand::command::{Grasp, Held, Open, ReadHeld};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector2, Vector3};
 use serde::Deserialize;
 
-use self::ahead::{At, Kept, Then};
+use self::{
+    ahead::{At, Kept, Then, here},
+    sight::Lesson,
+};
 use crate::wire::{DISC_M, Errand, Hindrance, Spot, TABLE_M};
 
 /// The middle of the pads is so far above the lower side of the lowest disc that they hold, m.
@@ -71,6 +74,8 @@ pub struct ArmArgs {
     touch: Vec<String>,
     /// The camera on the hand, which looks at what is grasped from above it; none looks without it.
     wrist: Option<WristArgs>,
+    #[serde(skip)]
+    lesson: Cell<Lesson>,
     /// Where the arm waits, degrees of its joints.
     park_deg: Vec<f64>,
     /// How long an MCS that is gone, and may be started again, is waited for, s.
@@ -168,6 +173,11 @@ impl Stand {
         let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn_deg.to_radians());
         Isometry3::from_parts(Translation3::new(x, y, self.bottom + PADS_M), turn * down)
     }
+
+    /// The same, turned as the tool is.
+    fn turned_as(&self, tool: &Isometry3<f64>) -> Isometry3<f64> {
+        Isometry3::from_parts(self.pose(0.0).translation, tool.rotation)
+    }
 }
 
 /// Whether another way may not be tried after such a failure: somebody stopped the arm, or it does not work.
@@ -202,12 +212,7 @@ impl ArmArgs {
         coordinators::need_task(task, app, "real.paths", &self.paths, findings);
         self.gripper.check(task, app, findings);
         if let Some(wrist) = &self.wrist {
-            coordinators::need_task(task, app, "real.wrist.vsm", &wrist.vsm, findings);
-            if let Err((key, text)) = wrist.check() {
-                let place = task.args.locate(&format!("real.{key}"));
-                let finding = Finding::error("checkers::player::args", text);
-                findings.push(finding.at(place.unwrap_or_else(|| task.place.clone())));
-            }
+            wrist.check(task, app, "real.wrist", "checkers::player::args", findings);
         }
     }
 
@@ -233,8 +238,15 @@ impl ArmArgs {
                 Err((failure, end)) => return Err(of(end)(met.unwrap_or(failure))),
             };
             self.gripper.open(cx).await.map_err(of(0))?;
-            let seen = self.seen(cx, from, to).await;
-            let seen = seen.map_err(|(failure, end)| of(end)(failure))?;
+            let seen = match self.seen(cx, from, to).await {
+                Ok(seen) => seen,
+                Err((failure, end)) if forbids(failure.outcome) => return Err(of(end)(failure)),
+                Err((failure, _)) => {
+                    turns = turns.get(turn + 1..).unwrap_or_default();
+                    met = Some(failure);
+                    continue;
+                }
+            };
             let Err(failure) = self.down(cx, seen).await else {
                 return Ok(());
             };
@@ -257,6 +269,7 @@ impl ArmArgs {
         self.risen_now(cx, &arm).await?;
         self.up(&arm).await?;
         self.gripper.holds(cx).await?;
+        self.lesson.set(self.lesson.get().carried());
         self.above(cx, stand).await?;
         self.gripper.holds(cx).await?;
         match self.down(cx, stand).await {
@@ -370,7 +383,6 @@ impl ArmArgs {
         turns: &[f64],
         then: Then<'_>,
     ) -> Result<usize, (Failure, u8)> {
-        let here = |failure: Failure| (failure, 0);
         let arm = self.arm(cx);
         arm.acquire().await.map_err(here)?;
         let mut at = self.risen_now(cx, &arm).await.map_err(here)?;
@@ -423,7 +435,7 @@ impl ArmArgs {
     async fn down(&self, cx: &Context, stand: Stand) -> Result<(), Failure> {
         let arm = self.arm(cx);
         let now = arm.tool().await?;
-        let down = Isometry3::from_parts(stand.pose(0.0).translation, now.rotation);
+        let down = stand.turned_as(&now);
         for (way, speed) in self.downs(now, down) {
             self.go(&arm, way, speed, &self.touch).await?;
         }

@@ -310,8 +310,13 @@ impl Shown {
             };
             wrong |= sure && !seen.hand && reading.disc != truth;
         }
-        // Nobody takes a move for final as long as squares are unsure, where a hand covers them and is not known as one.
-        wrong |= table.hand && !seen.hand && !unsure;
+        // A hand that is not known as one makes unsure what is under its middle. Else it was overlooked.
+        let [x, y, _] = HAND_AT;
+        let far = |square: u8| apart(centre(square), [x, y]);
+        let under = (0..32).min_by(|one, other| far(*one).total_cmp(&far(*other)));
+        let under = under.and_then(|square| seen.squares.get(usize::from(square)));
+        let is_sure = under.is_some_and(|reading| reading.confidence >= SURE);
+        wrong |= table.hand && !seen.hand && is_sure;
         let count = match (wrong, unsure) {
             (true, _) => &mut self.looks.wrong,
             (_, true) => &mut self.looks.unsure,
@@ -490,8 +495,7 @@ mod tests {
     }
 
     #[test]
-    fn a_hand_that_is_not_known_as_one_is_no_error_where_squares_are_unsure_and_is_one_where_all_are_sure()
-     {
+    fn a_hand_that_is_not_known_as_one_is_an_error_unless_the_square_under_it_is_unsure() {
         let (mut table, mut shown) = (table(), shown(false));
         table.hand = true;
         shown.take(&table, 0.0);
@@ -501,9 +505,12 @@ mod tests {
             situation: read_of(&table),
         };
         shown.judge(&table, &looked);
-        assert_eq!(shown.looks.wrong, 1);
-        looked.situation.squares[17].confidence = 0.0;
+        // That another one is unsure is no excuse.
+        looked.situation.squares[1].confidence = 0.0;
         shown.judge(&table, &looked);
-        assert_eq!((shown.looks.wrong, shown.looks.unsure), (1, 1));
+        assert_eq!((shown.looks.wrong, shown.looks.unsure), (2, 0));
+        looked.situation.squares[22].confidence = 0.0;
+        shown.judge(&table, &looked);
+        assert_eq!((shown.looks.wrong, shown.looks.unsure), (2, 1));
     }
 }

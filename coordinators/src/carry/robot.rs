@@ -216,7 +216,7 @@ impl NetArgs for RobotArgs {
             crate::need_task(task, app, "planner", &self.planner, findings);
         }
         if let Some(wrist) = &self.wrist {
-            crate::need_task(task, app, "wrist", &wrist.vsm, findings);
+            wrist.check(task, app, "wrist", "coordinators::carry::robot", findings);
         }
         let mut wrong = |key: &str, text: String| {
             let place = task.args.locate(key).unwrap_or_else(|| task.place.clone());
@@ -224,9 +224,6 @@ impl NetArgs for RobotArgs {
         };
         if let Err((key, text)) = self.ways.check() {
             wrong(&key, text);
-        }
-        if let Some(Err((key, text))) = self.wrist.as_ref().map(WristArgs::check) {
-            wrong(key, text);
         }
         for (key, value) in [("arch_m", self.arch_m), ("gentle_m", self.gentle_m)] {
             if !(0.0..=2.0).contains(&value) {

@@ -3,7 +3,7 @@
 use checkers::{Colour, Look, Sight, Status, Verdict};
 
 use crate::{
-    play::{CROWN, Play, SAID_AGAIN, STRAIGHT},
+    play::{ALL_STRAIGHT, CROWN, Play, SAID_AGAIN, STRAIGHT},
     state::{End, Phase, Task},
     wire::{Gaze, Hue, SURE, Situation, apart, centre},
 };
@@ -27,6 +27,7 @@ impl Play {
         // Whether a disc still stands crooked is seen anew.
         self.state.tasks.retain(|task| !task.is_push());
         if seen.moved {
+            self.beyond.clear();
             self.watch.again();
             self.tell("the board was moved: I look where it is".to_owned());
             return;
@@ -66,15 +67,15 @@ impl Play {
         };
         let crooked = squares.iter().copied().filter(is_crooked);
         let crooked: Vec<u8> = crooked.collect();
-        // Where all discs stand aside, nothing is dark: the board was moved under them.
+        // Where most of them are discs that stand aside, nothing is dark: the board was moved under them.
         let is_aside = |square: &&u8| {
             let reading = seen.squares.get(usize::from(**square));
-            reading.is_some_and(|reading| {
-                reading.disc.is_some() && apart(reading.at, centre(**square)) > STANDS_ASIDE_M
-            })
+            reading.is_some_and(|reading| apart(reading.at, centre(**square)) > STANDS_ASIDE_M)
         };
-        let is_dark = squares.len() - crooked.iter().filter(is_aside).count() > MANY;
-        if !is_dark
+        let are_many = squares.len() > MANY;
+        let are_aside = 2 * crooked.iter().filter(is_aside).count() > squares.len();
+        let is_dark = are_many && !are_aside;
+        if !are_many
             && !self.dry
             && self.state.pushed < self.pushes
             && let Some(square) = crooked.first()
@@ -100,6 +101,8 @@ impl Play {
                 "I cannot see {} well",
                 self.numbers(squares.iter().copied())
             )
+        } else if are_many {
+            format!("the discs stand crooked: {ALL_STRAIGHT}")
         } else {
             let numbers = self.numbers(crooked);
             format!("a disc stands crooked: {STRAIGHT}{numbers}")
@@ -445,21 +448,24 @@ mod tests {
     }
 
     #[test]
-    fn a_lost_disc_beyond_the_arms_reach_is_left_and_people_put_another_one_when_nobody_brings_it_nearer()
+    fn a_lost_disc_beyond_the_arms_reach_is_left_when_nobody_brings_it_nearer_and_another_one_is_asked_for()
      {
         let mut play = lost();
         let mut seen = situation(&play);
-        seen.strays = vec![(Hue::Light, [0.0, 0.05])];
+        let lies = [0.0, 0.05];
+        seen.strays = vec![(Hue::Light, lies)];
         let far = Hindrance::told(Why::OutOfReach(0));
-        play.judge(&seen);
-        play.hindered(&far);
-        assert!(play.state.last.0.contains(MIDDLE), "{:?}", play.state.last);
         // Somebody has time to push the board.
-        for _ in 1..SAID_AGAIN {
+        for tried in 0..SAID_AGAIN / 2 {
+            play.judge(&seen);
+            assert_eq!(play.state.found, Some(lies), "{tried}");
             play.hindered(&far);
-            assert_eq!(play.state.found, Some([0.0, 0.05]));
+            assert!(play.state.last.0.contains(MIDDLE), "{:?}", play.state.last);
         }
-        play.hindered(&far);
+        for _ in 0..2 {
+            play.judge(&seen);
+            play.hindered(&far);
+        }
         for _ in 0..=SEARCHES {
             play.judge(&seen);
             assert_eq!(play.state.found, None);
@@ -469,16 +475,22 @@ mod tests {
             said.contains("out of my reach: please put a disc of White on 18"),
             "{said}"
         );
-        // One that lies elsewhere is fetched.
+        // One that lies elsewhere is fetched, and all of them when the board has been moved.
         seen.strays.push((Hue::Light, [0.06, 0.0]));
         play.judge(&seen);
         assert_eq!(play.state.found, Some([0.06, 0.0]));
+        seen.strays.pop();
+        seen.moved = true;
+        play.judge(&seen);
+        seen.moved = false;
+        play.judge(&seen);
+        assert_eq!(play.state.found, Some(lies));
     }
 
     #[test]
     fn where_all_discs_stand_aside_people_are_asked_to_put_them_right_and_where_none_does_it_is_too_dark()
      {
-        for (off, words) in [(0.01, STRAIGHT), (0.0, "too dark")] {
+        for (off, words) in [(0.01, ALL_STRAIGHT), (0.0, "too dark")] {
             let mut play = play("W:W21-32:B1-12");
             let mut seen = situation(&play);
             for (square, reading) in (0..).zip(&mut seen.squares) {

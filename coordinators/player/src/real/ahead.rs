@@ -44,6 +44,11 @@ impl At {
     }
 }
 
+/// A failure at the first end of a carry.
+pub fn here(failure: Failure) -> (Failure, u8) {
+    (failure, 0)
+}
+
 /// A way down to a place, from the height at which the arm goes to and fro.
 #[derive(Debug, Clone, Copy)]
 pub struct Way {
@@ -155,6 +160,17 @@ impl ArmArgs {
         })
     }
 
+    /// That motions from where the arm stands lead too near to nothing.
+    pub(super) async fn are_clear(
+        &self,
+        cx: &Context,
+        arm: &Arm<'_>,
+        motions: Vec<Plan>,
+    ) -> Result<(), Failure> {
+        let at = At::now(arm).await?;
+        self.ahead(cx, &at.joints, motions).await.map(|_| ())
+    }
+
     /// Straight up from there to where the arm goes to and fro, if it is not there yet.
     pub(super) fn rise(&self, tool: Isometry3<f64>) -> Option<(Isometry3<f64>, PathKind)> {
         let up = at_height(tool, TRAVEL_M);
@@ -261,7 +277,7 @@ impl ArmArgs {
 
     /// Where the arm is when it has gone down to a place from above it, turned as it is.
     pub(super) async fn lowered(&self, cx: &Context, at: &At, stand: Stand) -> Result<At, Failure> {
-        let down = Isometry3::from_parts(stand.pose(0.0).translation, at.tool.rotation);
+        let down = stand.turned_as(&at.tool);
         let downs = self.downs(at.tool, down);
         let motions = downs.map(|(way, speed)| self.motion(way, speed));
         Ok(At {

@@ -90,9 +90,9 @@ pub fn play_with(
 }
 
 /// A handler that does something beside a game.
-struct Beside<F>(F);
+struct Companion<F>(F);
 
-impl<F, R> EventHandler for Beside<F>
+impl<F, R> EventHandler for Companion<F>
 where
     F: Fn(Context) -> R + 'static,
     R: Future<Output = ()> + 'static,
@@ -115,7 +115,7 @@ pub fn beside<R: Future<Output = ()> + 'static>(
     name: &str,
     run: impl Fn(Context) -> R + Clone + Send + Sync + 'static,
 ) {
-    registry.handler(name, &[], move |_| Ok(Beside(run.clone())));
+    registry.handler(name, &[], move |_| Ok(Companion(run.clone())));
 }
 
 /// How a game of an app ends.

@@ -96,10 +96,10 @@ fn record_from(folder: &Path, fen: &str, plies: usize) -> String {
 }
 
 /// Where the middle of each disc on the board is beside that of a square, in the board's frame, m.
-type Beside = Arc<Mutex<Vec<[f64; 2]>>>;
+type Offsets = Arc<Mutex<Vec<[f64; 2]>>>;
 
 /// Pushes all discs on the board aside, m, when the arm sets out for the second time; notes how they stand.
-async fn push_aside(cx: Context, by: [f64; 2], beside: Beside) {
+async fn push_aside(cx: Context, by: [f64; 2], offsets: Offsets) {
     let arm = Manipulator::find(&cx, "mcs").await.unwrap();
     let begin = arm.position().await.unwrap().joints;
     let world = cx.task("world").await.unwrap();
@@ -136,30 +136,30 @@ async fn push_aside(cx: Context, by: [f64; 2], beside: Beside) {
             [at.x, at.y].map(|at| (at - 0.03 + 0.24).rem_euclid(0.06))
         });
         let off = off.map(|off| off.map(|at| if at > 0.03 { at - 0.06 } else { at }));
-        *beside.lock().unwrap() = off.collect();
+        *offsets.lock().unwrap() = off.collect();
     }
 }
 
 #[test]
 fn a_disc_that_is_pushed_aside_when_the_arm_has_set_out_is_seen_by_the_hand_and_set_down_in_the_middle()
  {
-    let beside = Beside::default();
+    let offsets = Offsets::default();
     let sets = [
         "task.player_daemon.handler=\"test.pusher\"",
         "task.operator.args.within_s=46",
     ];
-    let shared = Arc::clone(&beside);
+    let shared = Arc::clone(&offsets);
     play::simulated("checkers-hands.toml", 1, &sets, &[], |registry| {
         play::beside(registry, "test.pusher", move |cx| {
             push_aside(cx, [0.004, 0.004], Arc::clone(&shared))
         });
     });
-    let beside = beside.lock().unwrap();
-    let off = beside.iter().map(|[x, y]| x.hypot(*y));
+    let offsets = offsets.lock().unwrap();
+    let off = offsets.iter().map(|[x, y]| x.hypot(*y));
     let (middle, aside): (Vec<f64>, Vec<f64>) = off.partition(|off| *off < 0.002);
     // The camera has learned what it sees with the disc before, which was pushed aside, too.
-    assert_eq!((middle.len(), aside.len()), (1, 23), "{beside:?}");
-    assert!(aside.iter().all(|off| *off > 0.005), "{beside:?}");
+    assert_eq!((middle.len(), aside.len()), (1, 23), "{offsets:?}");
+    assert!(aside.iter().all(|off| *off > 0.005), "{offsets:?}");
 }
 
 #[test]
