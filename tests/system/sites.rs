@@ -383,13 +383,13 @@ impl Wire {
     /// The addresses of north and south on it.
     const ADDRESSES: [&'static str; 2] = ["10.9.0.1", "10.9.0.2"];
 
-    /// Two namespaces and what joins them.
+    /// Two namespaces and what joins them, for a test that is known by how long it cuts the wire.
     ///
     /// # Errors
     /// The first namespace is not permitted. Whatever fails after that fails the test.
-    fn new() -> Result<Self, String> {
-        let own = std::process::id();
-        let wire = Self(["north", "south"].map(|site| format!("ctos-{own}-{site}")));
+    fn new(cut: Duration) -> Result<Self, String> {
+        let (own, cut) = (std::process::id(), cut.as_secs());
+        let wire = Self(["north", "south"].map(|site| format!("ctos-{own}-{cut}-{site}")));
         let [north, south] = &wire.0;
         ip(&format!("netns add {north}"))?;
         ip(&format!("netns add {south}")).unwrap();
@@ -423,7 +423,7 @@ impl Drop for Wire {
 
 /// The cut of a wire between two network namespaces: packets are lost, and connections break.
 fn cut_on_a_wire(time: Duration) {
-    let wire = match Wire::new() {
+    let wire = match Wire::new(time) {
         Ok(wire) => wire,
         Err(error) => {
             let why = "left out, because this host permits no network namespaces";
