@@ -237,6 +237,7 @@ const WAYS: &[(&str, Then)] = &[
     ("ctos boot configs/checkers-seen.toml", ComesUp),
     ("ctos sim configs/checkers-seen.toml --seed 7", Ends),
     ("ctos boot configs/checkers-hands.toml", ComesUp),
+    ("ctos boot configs/checkers-fingers.toml", ComesUp),
     (
         "ctos sim configs/checkers.toml --set task.player.args.opponent=program --seeds 0..3 --json",
         Ends,

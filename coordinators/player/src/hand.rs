@@ -38,7 +38,11 @@ async fn grasp(action: Act) -> Acted {
     } = InRoom::of(&action);
     let cx = action.cx();
     if let Some(gripper) = &*real {
-        return gripper.grasp(cx).await;
+        let grasped = gripper.grasp(cx).await;
+        if let Err(error) = &grasped {
+            tracing::warn!(%error, "the hand has grasped nothing");
+        }
+        return grasped;
     }
     let Errand { number, discs, .. } = wire::fetch(cx, &store, wire::ERRAND).await?;
     let close = wire::Close {

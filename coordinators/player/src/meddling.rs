@@ -16,7 +16,7 @@ use crate::{
     room::{Inner, show},
     shown::{hand_at, is_disc},
     table::Table,
-    wire::{self, BOARD_M, DISC_M, TABLE_M, apart},
+    wire::{self, BOARD_M, TABLE_M, apart},
 };
 
 /// What is higher than this is in the arm's fingers, m: no stack is so high.
@@ -32,9 +32,8 @@ const ROOM_M: f64 = 0.2;
 const BRAKES: Duration = Duration::from_millis(600);
 const LOOK: Duration = Duration::from_millis(200);
 const LOOKS: u32 = 20;
-/// How often it is looked what presses on the arm, and what the links are named that take discs.
+/// How often it is looked what presses on the arm.
 const TOUCHES: Duration = Duration::from_millis(45);
-const JAW: &str = "jaw";
 
 /// What befalls the arm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -100,7 +99,7 @@ pub async fn bodies(cx: &Context, inner: &RefCell<Inner>) -> Result<Vec<Body>, H
     wire::ask(cx, &world, ReadBodies {}).await
 }
 
-/// Counts what presses on the arm besides its jaws, for the referee.
+/// Counts what presses on the arm besides the links that hold discs, for the referee.
 pub async fn watch_touches(cx: Context, inner: Rc<RefCell<Inner>>) {
     while !cx.is_stopping() {
         cx.sleep(TOUCHES).await;
@@ -108,11 +107,7 @@ pub async fn watch_touches(cx: Context, inner: Rc<RefCell<Inner>>) {
         let Ok(world) = world else { return };
         // A world that does not answer says nothing of touches.
         let touches = wire::ask(&cx, &world, ReadTouch { arm: None }).await;
-        let links = touches.into_iter().flatten().map(|touch| touch.link);
-        let pressed = &mut inner.borrow_mut().table.truth.pressed;
-        for link in links.filter(|link| !link.contains(JAW)) {
-            *pressed.entry(link).or_default() += 1;
-        }
+        inner.borrow_mut().note(touches.into_iter().flatten());
     }
 }
 
@@ -130,9 +125,10 @@ async fn knock(cx: &Context, inner: &Rc<RefCell<Inner>>, to: [f64; 2]) -> Handle
         let (lies, world) = {
             let inner = &mut *inner.borrow_mut();
             inner.table.truth.slipped += u32::try_from(held.len()).unwrap_or(u32::MAX);
+            let disc_m = inner.disc_m();
             let mut with = Vec::new();
             let lies = held.iter();
-            let lies = lies.map(|_| fallen(&mut inner.table, to, &mut with));
+            let lies = lies.map(|_| fallen(&mut inner.table, to, &mut with, disc_m));
             let lies: Vec<_> = lies.collect();
             (lies, inner.world()?)
         };
@@ -149,7 +145,12 @@ async fn knock(cx: &Context, inner: &Rc<RefCell<Inner>>, to: [f64; 2]) -> Handle
 }
 
 /// Where what falls comes to lie, free of all that stands and of what has fallen with it.
-fn fallen(table: &mut Table, to: [f64; 2], with: &mut Vec<[f64; 2]>) -> Isometry3<f64> {
+fn fallen(
+    table: &mut Table,
+    to: [f64; 2],
+    with: &mut Vec<[f64; 2]>,
+    disc_m: f64,
+) -> Isometry3<f64> {
     let board = table.board;
     for _ in 0..40 {
         let at = [
@@ -162,7 +163,7 @@ fn fallen(table: &mut Table, to: [f64; 2], with: &mut Vec<[f64; 2]>) -> Isometry
         let free = others.all(|other| apart(other, at) > FREE_M);
         if free && apart([x, y], to) > FINGERS_M && table.rng.random_bool(0.85) {
             with.push(at);
-            return Translation3::new(x, y, TABLE_M + BOARD_M + 0.6 * DISC_M).into();
+            return Translation3::new(x, y, TABLE_M + BOARD_M + 0.6 * disc_m).into();
         }
     }
     let y = table.rng.random_range(-4.0..-1.0);

@@ -13,7 +13,7 @@ use coordinators::{
 };
 use ctos::{
     config::{App, TaskConfig},
-    diagnostic::Findings,
+    diagnostic::{Finding, Findings},
     message::Command,
     task::{Context, HandlerError},
 };
@@ -30,14 +30,15 @@ use crate::wire::{DISC_M, Errand, Hindrance, Spot, TABLE_M};
 
 /// The middle of the pads is so far above the lower side of the lowest disc that they hold, m.
 const PADS_M: f64 = 0.016;
-/// So high, in the arm's base frame, the tool goes to and fro, m: what it holds passes 70 mm above the highest stack.
+/// So high, in the arm's base frame, the tool goes to and fro, m: what it holds passes 30 mm or more above the highest stack.
 const TRAVEL_M: f64 = 0.53;
 /// The last of the ways down is gone gently, m.
 const GENTLE_M: f64 = 0.015;
 /// What is felt so little above where a disc should stand is that it stands, m.
 const EARLY_M: f64 = 0.006;
-/// Turns of the gripper about the vertical: the first with which the arm gets there, degrees.
-const TURNS_DEG: [f64; 4] = [0.0, 90.0, 45.0, -45.0];
+/// Turns of the gripper about the vertical: the first with which the arm gets there, in parts of the turn after which its fingers
+/// stand as before.
+const TURNS: [f64; 4] = [0.0, 0.5, 0.25, -0.25];
 /// Diameter of a disc, and by how much what is held may differ, m.
 const DISC_WIDTH_M: f64 = 0.04;
 const TOLERANCE_M: f64 = 0.004;
@@ -62,6 +63,12 @@ pub struct ArmArgs {
     /// Its gripper, which is opened before the arm goes down.
     #[serde(default)]
     gripper: GripperArgs,
+    /// How many fingers or jaws it has, evenly about the tool.
+    #[serde(default = "fingers")]
+    fingers: u8,
+    /// How high a disc is, m.
+    #[serde(default = "disc_m")]
+    disc_m: f64,
     /// Fractions of full speed: to and fro, up and down, and on the last of the ways down.
     #[serde(default = "speed")]
     speed: f64,
@@ -116,6 +123,14 @@ fn paths_task() -> String {
     "paths".to_owned()
 }
 
+const fn fingers() -> u8 {
+    2
+}
+
+pub(crate) const fn disc_m() -> f64 {
+    DISC_M
+}
+
 const fn speed() -> f64 {
     0.6
 }
@@ -144,9 +159,8 @@ pub struct Stand {
 }
 
 impl Stand {
-    /// The ends of an errand, whose places the transform has found.
-    #[must_use]
-    pub fn both(errand: &Errand, points: &[[f64; 2]; 2]) -> [Self; 2] {
+    /// The ends of an errand, whose places the transform has found, and discs so high, m.
+    fn both(errand: &Errand, points: &[[f64; 2]; 2], disc_m: f64) -> [Self; 2] {
         let [from, to] = *points;
         let [under_from, under_to] = errand.beneath();
         let stand = |at, spot: Spot, below: u8| {
@@ -156,7 +170,7 @@ impl Stand {
             };
             Self {
                 at,
-                bottom: floor + f64::from(below) * DISC_M,
+                bottom: floor + f64::from(below) * disc_m,
                 single: below == 0 && errand.discs == 1,
             }
         };
@@ -210,10 +224,39 @@ impl ArmArgs {
         };
         keys.check(task, app, "checkers::player::args", findings);
         coordinators::need_task(task, app, "real.paths", &self.paths, findings);
+        let mut wrong = |key: &str, text: String| {
+            let place = task.args.locate(key).unwrap_or_else(|| task.place.clone());
+            findings.push(Finding::error("checkers::player::args", text).at(place));
+        };
+        if self.fingers < 2 {
+            let text = format!("`real.fingers` is {}, and two grasp at least", self.fingers);
+            wrong("real.fingers", text);
+        }
+        // Two of them, a king, are between pads and palm.
+        if !(self.disc_m > 0.0 && self.disc_m <= 0.02) {
+            let text = format!("`real.disc_m` is {}; 0.02 m is the most", self.disc_m);
+            wrong("real.disc_m", text);
+        }
         self.gripper.check(task, app, findings);
         if let Some(wrist) = &self.wrist {
             wrist.check(task, app, "real.wrist", "checkers::player::args", findings);
         }
+    }
+
+    /// The ends of an errand, whose places the transform has found.
+    #[must_use]
+    pub fn stands(&self, errand: &Errand, points: &[[f64; 2]; 2]) -> [Stand; 2] {
+        Stand::both(errand, points, self.disc_m)
+    }
+
+    /// The turn after which the fingers stand as before, degrees.
+    fn period_deg(&self) -> f64 {
+        360.0 / f64::from(self.fingers)
+    }
+
+    /// Turns of the gripper in the order in which they are tried, degrees.
+    fn turns_deg(&self) -> [f64; 4] {
+        TURNS.map(|part| part * self.period_deg())
     }
 
     fn arm<'a>(&'a self, cx: &'a Context) -> Arm<'a> {
@@ -227,7 +270,8 @@ impl ArmArgs {
     /// With open jaws around what stands there, if all of the carry can be done.
     pub async fn reach(&self, cx: &Context, from: Stand, to: Stand) -> Result<(), Hindrance> {
         let of = |end: u8| move |failure: Failure| Hindrance::of(&failure, end);
-        let (mut turns, mut met) = (TURNS_DEG.as_slice(), None);
+        let all = self.turns_deg();
+        let (mut turns, mut met) = (all.as_slice(), None);
         loop {
             let turn = match self.above_turned(cx, from, turns, Then::Carry(to)).await {
                 Ok(turn) => turn,
@@ -371,7 +415,8 @@ impl ArmArgs {
 
     /// To above a place, turned so that the arm gets down there.
     async fn above(&self, cx: &Context, stand: Stand) -> Result<(), Failure> {
-        let above = self.above_turned(cx, stand, &TURNS_DEG, Then::Nothing);
+        let turns = self.turns_deg();
+        let above = self.above_turned(cx, stand, &turns, Then::Nothing);
         above.await.map(|_| ()).map_err(|(failure, _)| failure)
     }
 

@@ -10,7 +10,7 @@ use pnt::library::{Acted, Action, Library};
 
 use crate::{
     coordinator::{Functions, InRoom},
-    real::{ArmArgs, Stand},
+    real::ArmArgs,
     wire::{self, Errand, Hindrance, Why},
 };
 
@@ -100,7 +100,7 @@ async fn gone(action: &Act, way: Option<Way>) -> Result<(), Hindrance> {
         };
     };
     let errand: Errand = wire::fetch(cx, &store, wire::ERRAND).await?;
-    let [from, to] = Stand::both(&errand, &points);
+    let [from, to] = arm.stands(&errand, &points);
     match way {
         Way::To(1) => {
             let transferred = arm.transfer(cx, to).await;

@@ -11,7 +11,7 @@ use ctos::{
     registry::Registry,
     task::{Context, EventHandler, Handled, HandlerError, Phase},
 };
-use mcs_hand::command::{LightRoom, PlaceBody};
+use mcs_hand::command::{LightRoom, PlaceBody, Touch};
 use rand::RngExt;
 use scene::{FollowScene, Stage};
 use serde::Deserialize;
@@ -26,7 +26,8 @@ use crate::{
     shown::{Shown, ShownArgs, is_disc},
     table::{Chances, Table},
     wire::{
-        self, Close, DragDisc, FIELD_M, Go, Hear, Hue, Looked, Open, See, Shine, Shove, Truth, Why,
+        self, Close, DISC_M, DragDisc, FIELD_M, Go, Hear, Hue, Looked, Open, See, Shine, Shove,
+        Truth, Why,
     },
 };
 
@@ -446,6 +447,27 @@ impl Inner {
     /// Whether arm and hand are those of a world that moves by itself.
     pub fn is_real(&self) -> bool {
         self.shown.as_ref().is_some_and(|shown| shown.args.real)
+    }
+
+    /// How high a disc is, m.
+    pub fn disc_m(&self) -> f64 {
+        let shown = self.shown.as_ref();
+        shown.map_or(DISC_M, |shown| shown.args.disc_m)
+    }
+
+    /// Counts what presses on the arm besides the links that hold discs.
+    pub fn note(&mut self, touches: impl Iterator<Item = Touch>) {
+        let holds = |link: &str| {
+            let mut holding = self.shown.iter().flat_map(|shown| &shown.args.holding);
+            holding.any(|own| link.contains(own.as_str()))
+        };
+        for Touch { link, force_n } in touches.filter(|touch| !holds(&touch.link)) {
+            let pressed = &mut self.table.truth.pressed;
+            if !pressed.contains_key(&link) {
+                tracing::warn!(link, ?force_n, "something presses on the arm");
+            }
+            *pressed.entry(link).or_default() += 1;
+        }
     }
 
     /// Somebody in the room makes the robot's move. A person at a display drags discs instead.

@@ -8,8 +8,9 @@ use nalgebra::{Isometry3, Matrix4, Translation3, UnitQuaternion, Vector3};
 use serde::Deserialize;
 
 use crate::{
+    real::disc_m,
     table::{Stack, Table, table_at},
-    wire::{BOARD_M, DISC_M, Hue, Looked, Looks, Pose, SURE, TABLE_M, apart, centre},
+    wire::{BOARD_M, Hue, Looked, Looks, Pose, SURE, TABLE_M, apart, centre},
 };
 
 /// Arguments.
@@ -23,9 +24,19 @@ pub struct ShownArgs {
     /// Whether arm and hand are real, and move what is there.
     #[serde(default)]
     pub real: bool,
+    /// How high a disc is, m.
+    #[serde(default = "disc_m")]
+    pub disc_m: f64,
+    /// Which links of a real hand hold discs, by parts of their names: what presses on others makes a game untrue.
+    #[serde(default = "holding")]
+    pub holding: Vec<String>,
     /// The client interface of a real arm: somebody may stop it, and switch it on.
     #[serde(default = "mcs")]
     pub mcs: String,
+}
+
+fn holding() -> Vec<String> {
+    vec!["jaw".to_owned()]
 }
 
 fn mcs() -> String {
@@ -109,6 +120,8 @@ impl Shown {
             world: String::new(),
             eye: [0.0; 3],
             real: false,
+            disc_m: disc_m(),
+            holding: holding(),
             mcs: mcs(),
         })
     }
@@ -183,7 +196,7 @@ impl Shown {
         let first = FIRST + DISCS * usize::from(hue == Hue::Dark);
         let mut free: Vec<usize> = (first..first + DISCS).collect();
         let mut missing = Vec::new();
-        for pose in places(table, hue) {
+        for pose in places(table, hue, self.args.disc_m) {
             let far = |nth: &usize| {
                 let body = self.bodies.get(*nth);
                 body.map_or(f64::INFINITY, |body| {
@@ -346,14 +359,14 @@ fn hand(table: &Table) -> Isometry3<f64> {
 }
 
 /// Where the discs of a colour are to be.
-fn places(table: &Table, hue: Hue) -> Vec<Isometry3<f64>> {
+fn places(table: &Table, hue: Hue, disc_m: f64) -> Vec<Isometry3<f64>> {
     let mut all = Vec::new();
     for stack in &table.stacks {
         let floor = TABLE_M + if stack.on_board { BOARD_M } else { 0.0 };
         let heights = stack.discs.iter().enumerate();
         let own = heights.filter(|(_, other)| **other == hue);
         all.extend(own.map(|(height, _)| {
-            let z = floor + DISC_M * (height as f64 + 0.5);
+            let z = floor + disc_m * (height as f64 + 0.5);
             at(table_at(stack, &table.board), z, 0.0)
         }));
     }
@@ -385,6 +398,8 @@ mod tests {
             world: "world".to_owned(),
             eye: [0.5, -0.25, 2.1],
             real,
+            disc_m: disc_m(),
+            holding: holding(),
             mcs: mcs(),
         })
     }

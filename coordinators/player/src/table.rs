@@ -6,7 +6,8 @@ use rand_chacha::ChaCha8Rng;
 use serde::Deserialize;
 
 use crate::wire::{
-    ASIDE_M, FIELD_M, HIGH, Hue, MARKERS, Picture, Pose, Spot, TrueTable, Why, apart, centre,
+    ASIDE_M, FIELD_M, Hue, MARKERS, Picture, Pose, SPARE_STACKS, Spot, TrueTable, Why, apart,
+    centre,
 };
 use crate::{referee::DISCS, state::SPARE};
 
@@ -149,12 +150,13 @@ impl Table {
         self.stacks.clear();
         self.away.clear();
         for hue in [Hue::Light, Hue::Dark] {
-            for below in (0..SPARE).step_by(usize::from(HIGH)) {
-                let at = Spot::Spare(hue).of_disc(&self.board, below);
+            for stack in 0..SPARE_STACKS {
+                let at = Spot::Spare(hue).of_disc(&self.board, stack);
+                let discs = (stack..SPARE).step_by(usize::from(SPARE_STACKS)).count();
                 self.stacks.push(Stack {
                     on_board: false,
                     at,
-                    discs: vec![hue; usize::from(HIGH)],
+                    discs: vec![hue; discs],
                 });
             }
         }

@@ -184,7 +184,7 @@ impl Spot {
         let [x, y] = self.on_table(board);
         match self {
             Self::Spare(_) => {
-                let (there, away) = SPARES[usize::from(below / HIGH) % SPARES.len()];
+                let (there, away) = SPARES[usize::from(below % SPARE_STACKS)];
                 [there, away.copysign(y)]
             }
             _ => [x, y],
@@ -192,9 +192,10 @@ impl Spot {
     }
 }
 
-/// Where the stacks of spare discs stand at Black's side of the table, m, and how many discs each has.
-const SPARES: [(f64, f64); 3] = [(0.53, 0.51), (0.53, 0.575), (0.595, 0.51)];
-pub const HIGH: u8 = 4;
+/// Where the stacks of spare discs stand at Black's side of the table, m. They are used evenly: the elbow of a finger around the last disc
+/// of one would meet another that is much higher.
+const SPARES: [(f64, f64); SPARE_STACKS as usize] = [(0.53, 0.51), (0.53, 0.575), (0.595, 0.51)];
+pub const SPARE_STACKS: u8 = 3;
 
 /// What lies beyond this to both sides of the table is no part of the game.
 pub const ASIDE_M: f64 = 0.46;
@@ -393,7 +394,7 @@ pub struct TrueTable {
     pub errors: Vec<String>,
     /// How often arm and person's hand were over the table at the same time.
     pub met: u32,
-    /// How often it was seen that something pressed on a link of a real arm besides its jaws, which take discs.
+    /// How often it was seen that something pressed on a link of a real arm that holds no discs.
     pub pressed: BTreeMap<String, u32>,
     /// Looks of cameras at the board.
     pub looks: Looks,
@@ -519,7 +520,7 @@ impl Errand {
     #[must_use]
     pub fn beneath(&self) -> [u8; 2] {
         let of = |spot: Spot, below: u8| match spot {
-            Spot::Spare(_) => below % HIGH,
+            Spot::Spare(_) => below / SPARE_STACKS,
             _ => below,
         };
         let [from, to] = self.below;

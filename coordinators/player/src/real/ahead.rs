@@ -16,7 +16,7 @@ use mcs_path::{
 };
 use nalgebra::{Isometry3, Matrix4, UnitQuaternion, Vector3};
 
-use super::{ArmArgs, Stand, TRAVEL_M, TURNS_DEG, at_height, forbids};
+use super::{ArmArgs, Stand, TRAVEL_M, at_height, forbids};
 
 /// Farther round than this the arm swings first, rad. The nearest joints may be those of an arm that reaches over its shoulder:
 /// what it carries would be turned upside down on the way.
@@ -105,21 +105,23 @@ impl Kept {
     }
 }
 
-/// Poses down at a place, each with the index of its turn, in the order in which they are tried. A half turn more is the same to a
-/// gripper: the nearer of the two to how it is turned now comes first.
-fn turned(
+/// Poses down at a place, each with the index of its turn, in the order in which they are tried. After a turn by `period_deg` the
+/// fingers stand as before: of these poses the nearest to how the gripper is turned now comes first.
+pub fn turned(
     stand: Stand,
     turns: &[f64],
+    period_deg: f64,
     now: &UnitQuaternion<f64>,
-) -> impl Iterator<Item = (usize, Isometry3<f64>)> {
-    turns.iter().enumerate().flat_map(move |(nth, turn_deg)| {
-        let mut both = [*turn_deg, turn_deg + 180.0].map(|turn| stand.pose(turn));
-        both.sort_by(|one, other| {
-            let far = |pose: &Isometry3<f64>| pose.rotation.angle_to(now);
-            far(one).total_cmp(&far(other))
-        });
-        both.map(|pose| (nth, pose))
-    })
+) -> Vec<(usize, Isometry3<f64>)> {
+    let far = |pose: &Isometry3<f64>| pose.rotation.angle_to(now);
+    let of_turn = |(nth, turn_deg): (usize, &f64)| {
+        let periods = std::iter::successors(Some(0.0), |turn| Some(turn + period_deg));
+        let same = periods.take_while(|turn| *turn < 360.0);
+        let mut same: Vec<_> = same.map(|turn| stand.pose(turn_deg + turn)).collect();
+        same.sort_by(|one, other| far(one).total_cmp(&far(other)));
+        same.into_iter().map(move |pose| (nth, pose))
+    };
+    turns.iter().enumerate().flat_map(of_turn).collect()
 }
 
 impl ArmArgs {
@@ -248,7 +250,8 @@ impl ArmArgs {
                 stand,
             })
         };
-        turned(stand, turns, &now)
+        turned(stand, turns, self.period_deg(), &now)
+            .into_iter()
             .flat_map(|(turn, down)| way(turn, down))
             .collect()
     }
@@ -289,7 +292,7 @@ impl ArmArgs {
     /// That what is grasped and lifted there can be set down at another place, and the arm goes back to where it waits.
     pub(super) async fn carries(&self, cx: &Context, at: At, to: Stand) -> Result<(), Failure> {
         let mut kept = Kept::default();
-        for way in self.ways(&at, to, &TURNS_DEG) {
+        for way in self.ways(&at, to, &self.turns_deg()) {
             let back = async {
                 let there = self.look(cx, &at, &way, None).await?;
                 let risen = self.risen(cx, there).await?;

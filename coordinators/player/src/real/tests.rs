@@ -50,10 +50,14 @@ fn block(name: &str, [x, y, z]: [f64; 3], edges: [f64; 3]) -> (String, Solid) {
 }
 
 impl Around {
-    /// With more things in the room.
+    /// With jaws, and with more things in the room.
     fn of_the_app(more: Vec<(String, Solid)>) -> Self {
+        Self::of("checkers-hands.toml", more)
+    }
+
+    fn of(app: &str, more: Vec<(String, Solid)>) -> Self {
         let configs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs");
-        let file = configs.join("checkers-hands.toml");
+        let file = configs.join(app);
         let app = config::load(&file, &[], &[("vss", &VssExpander)]).unwrap();
         let args = |task: &str| &app.task(task).unwrap().args;
         let guards = args("servo_arm").get("guards").unwrap();
@@ -94,7 +98,7 @@ impl Around {
     fn reach(&mut self, stand: Stand) -> Reach {
         let park = self.park(stand);
         let mut reach = Reach::Refused;
-        for turn in TURNS_DEG {
+        for turn in self.real.turns_deg() {
             let down = stand.pose(turn);
             let over = at_height(down, TRAVEL_M);
             let line = PathKind::StraightLine;
@@ -123,35 +127,46 @@ fn errand(spot: Spot, below: u8) -> Errand {
 }
 
 /// The places of the squares, on each a disc and one that is set on it.
-fn squares(board: &Pose) -> Vec<(Errand, Stand)> {
+fn squares(board: &Pose, disc_m: f64) -> Vec<(Errand, Stand)> {
+    let stand = |errand: &Errand| Stand::both(errand, &errand.ends(board), disc_m)[0];
     let all = (0..2).flat_map(|below| (0..32).map(move |square| (square, below)));
     let all = all.map(|(square, below)| errand(Spot::Board(centre(square)), below));
-    all.map(|errand| (errand, Stand::both(&errand, &errand.ends(board))[0]))
-        .collect()
+    all.map(|errand| (errand, stand(&errand))).collect()
 }
 
 /// Those of heaps and spare discs.
-fn heaps() -> Vec<(Errand, Stand)> {
+fn heaps(disc_m: f64) -> Vec<(Errand, Stand)> {
     let mut all = Vec::new();
     for hue in [Hue::Light, Hue::Dark] {
         let trays = (0..12).flat_map(|place| (0..2).map(move |below| (place, below)));
         all.extend(trays.map(|(place, below)| errand(Spot::Tray(hue, place), below)));
         all.extend((0..SPARE).map(|below| errand(Spot::Spare(hue), below)));
     }
-    let stand = |errand: &Errand| Stand::both(errand, &errand.ends(&MIDDLE))[0];
+    let stand = |errand: &Errand| Stand::both(errand, &errand.ends(&MIDDLE), disc_m)[0];
     all.into_iter()
         .map(|errand| (errand, stand(&errand)))
         .collect()
 }
 
+/// The games with hands: their apps, and how thick a pad or a fingertip is outwards and from side to side, m.
+const HANDS: [(&str, [f64; 2]); 2] = [
+    // A pad is 12 mm thick and 24 mm wide.
+    ("checkers-hands.toml", [0.012, 0.024]),
+    // A fingertip is a ball of 9 mm.
+    ("checkers-fingers.toml", [0.018, 0.018]),
+];
+
 #[test]
 fn every_square_heap_and_spare_disc_is_reached_clear_of_everything_when_the_board_is_in_the_middle()
 {
-    let mut around = Around::of_the_app(Vec::new());
-    let all = [squares(&MIDDLE), heaps()].concat();
-    assert_eq!(all.len(), 64 + 48 + 24);
-    for (errand, stand) in all {
-        assert_eq!(around.reach(stand), Reach::Clear, "{errand:?}");
+    for (app, _) in HANDS {
+        let mut around = Around::of(app, Vec::new());
+        let disc_m = around.real.disc_m;
+        let all = [squares(&MIDDLE, disc_m), heaps(disc_m)].concat();
+        assert_eq!(all.len(), 64 + 48 + 24);
+        for (errand, stand) in all {
+            assert_eq!(around.reach(stand), Reach::Clear, "{app} {errand:?}");
+        }
     }
 }
 
@@ -168,31 +183,69 @@ fn boards() -> Vec<Pose> {
 
 #[test]
 fn wherever_the_board_lies_each_square_has_a_way_that_is_clear_of_everything_or_none_at_all() {
-    let mut around = Around::of_the_app(Vec::new());
-    let mut refused = 0;
-    for board in boards() {
-        for (errand, stand) in squares(&board) {
-            match around.reach(stand) {
-                Reach::Clear => {}
-                Reach::Refused => refused += 1,
-                Reach::Meets(met) => panic!("{met:?} for {errand:?} on {board:?}"),
+    for (app, _) in HANDS {
+        let mut around = Around::of(app, Vec::new());
+        let mut refused = 0;
+        for board in boards() {
+            for (errand, stand) in squares(&board, around.real.disc_m) {
+                match around.reach(stand) {
+                    Reach::Clear => {}
+                    Reach::Refused => refused += 1,
+                    Reach::Meets(met) => panic!("{app}: {met:?} for {errand:?} on {board:?}"),
+                }
             }
         }
+        assert!(refused > 0, "some of these boards are too far away");
     }
-    assert!(refused > 0, "some of these boards are too far away");
 }
 
 #[test]
 fn open_fingers_are_clear_of_neighbours_of_squares_heaps_and_spare_discs_however_they_are_turned() {
-    // A pad is 12 mm thick and 24 mm wide; a disc has a radius of 20 mm.
-    let fingers = (0.5 * GripperArgs::default().open_m + 0.012).hypot(0.012);
-    let mut all: Vec<[f64; 2]> = heaps().iter().map(|(_, stand)| stand.at).collect();
-    all.extend(squares(&MIDDLE).iter().map(|(_, stand)| stand.at));
-    for one in &all {
-        for other in &all {
-            let off = crate::wire::apart(*one, *other);
-            let is_the_same = off < 1e-9;
-            assert!(is_the_same || off > fingers + 0.02, "{one:?} {other:?}");
+    for (app, [thick, wide]) in HANDS {
+        // A disc has a radius of 20 mm.
+        let open_m = Around::of(app, Vec::new()).real.gripper.open_m;
+        let fingers = (0.5 * open_m + thick).hypot(0.5 * wide);
+        let mut all: Vec<[f64; 2]> = heaps(DISC_M).iter().map(|(_, stand)| stand.at).collect();
+        all.extend(squares(&MIDDLE, DISC_M).iter().map(|(_, stand)| stand.at));
+        for one in &all {
+            for other in &all {
+                let off = crate::wire::apart(*one, *other);
+                let is_the_same = off < 1e-9;
+                let is_clear = is_the_same || off > fingers + 0.02;
+                assert!(is_clear, "{app}: {one:?} {other:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn turned_by_a_part_of_the_circle_that_brings_each_finger_to_another_it_is_the_same_grasp() {
+    let stand = Stand {
+        at: [0.5, 0.1],
+        bottom: 0.42,
+        single: true,
+    };
+    for (app, _) in HANDS {
+        let real = Around::of(app, Vec::new()).real;
+        let fingers = f64::from(real.fingers);
+        let turns = real.turns_deg();
+        // Whatever the turn is now, no finger goes farther round than half way to the next.
+        for now in 0..36 {
+            let now = stand.pose(f64::from(now) * 10.0).rotation;
+            let ways = ahead::turned(stand, &turns, real.period_deg(), &now);
+            assert_eq!(ways.len(), turns.len() * usize::from(real.fingers));
+            for (nth, _) in turns.iter().enumerate() {
+                let mut same = ways.iter().filter(|(turn, _)| *turn == nth);
+                let far = same.next().unwrap().1.rotation.angle_to(&now).to_degrees();
+                assert!(far <= 180.0 / fingers + 1e-6, "{app}: {far} degrees");
+            }
+        }
+        // No two turns are the same grasp.
+        for (nth, one) in turns.iter().enumerate() {
+            for other in &turns[nth + 1..] {
+                let off = (one - other).rem_euclid(real.period_deg());
+                assert!(off > 1.0 && real.period_deg() - off > 1.0, "{app}");
+            }
         }
     }
 }

@@ -80,8 +80,12 @@ fn a_thing_on_the_way_of_a_carry_is_named_and_the_arm_has_not_moved() {
 
 /// A game that is true, in which nothing but the jaws touched anything.
 fn game(seed: u64, sets: &[&str], faults: &[Fault]) -> Value {
-    let game = play::play("checkers-hands.toml", seed, sets, faults);
-    assert_eq!(game["ok"], true, "{game:#}");
+    game_of("checkers-hands.toml", seed, sets, faults)
+}
+
+fn game_of(app: &str, seed: u64, sets: &[&str], faults: &[Fault]) -> Value {
+    let game = play::play(app, seed, sets, faults);
+    assert_eq!(game["ok"], true, "{app}: {game:#}");
     game
 }
 
@@ -182,6 +186,16 @@ fn both_sides_are_crowned_with_spare_discs_and_kings_are_carried_and_capture() {
     let opponent = record_from(folder.path(), "W:W6,22:B11,27", 4);
     let game = game(1, &[&opponent], &[]);
     assert_eq!(game["plies"], 4);
+    let said = game["said"].to_string();
+    assert!(!said.contains("lost"), "{said}");
+}
+
+#[test]
+fn three_fingers_carry_single_discs_crown_a_man_and_carry_the_king_that_captures() {
+    let folder = tempfile::tempdir().unwrap();
+    let opponent = record_from(folder.path(), "W:W6,22:B11,27", 3);
+    let game = game_of("checkers-fingers.toml", 1, &[&opponent], &[]);
+    assert_eq!(game["plies"], 3);
     let said = game["said"].to_string();
     assert!(!said.contains("lost"), "{said}");
 }
