@@ -385,22 +385,25 @@ impl Control {
     ) -> (Point3<f64>, Vector3<f64>) {
         // Where a hand comes to rest that moves on with the goal and then brakes.
         let along = moving.try_normalize(0.0).unwrap_or_else(Vector3::zeros);
-        let braking = self.braking(joints, &along);
-        let brakes = moving * (0.5 * moving.norm() / braking);
+        let brakes = moving * (0.5 * moving.norm() / self.braking(joints, &along));
         let from = self.course.place;
         let way = goal + brakes - from;
-        let further = way.try_normalize(0.0).unwrap_or_else(Vector3::zeros) * SHORT;
-        let end = from + way + further;
-        if limits_at(&end).is_some() {
+        let ahead = way.try_normalize(0.0).unwrap_or_else(Vector3::zeros);
+        // And where one does that brakes now: behind a singularity on the way there may be reach again, in a posture without a way back.
+        let speed = self.course.velocity.dot(&ahead).max(0.0);
+        let now = ahead * (0.5 * speed * speed / self.braking(joints, &ahead));
+        let further = ahead * SHORT;
+        let mut is_short = |way: &Vector3<f64>| limits_at(&(from + way + further)).is_none();
+        let Some(way) = [now, way].into_iter().find(|way| is_short(way)) else {
             self.beyond = None;
             return (goal, moving);
-        }
-        if self.beyond.replace(end).is_none() {
+        };
+        if self.beyond.replace(from + way + further).is_none() {
             self.counts.held += 1;
         }
         let (mut good, mut part) = (0.0, 0.5);
         for halving in 2..=HALVINGS + 1 {
-            if limits_at(&(from + way * part + further)).is_some() {
+            if !is_short(&(way * part)) {
                 good = part;
             }
             let step = 0.5_f64.powi(halving as i32);
