@@ -31,7 +31,7 @@ impl Default for CourseArgs {
     fn default() -> Self {
         Self {
             speed: 1.0,
-            acceleration: 4.0,
+            acceleration: 6.0,
             settle_s: 0.05,
             closing: 0.3,
         }
@@ -125,12 +125,12 @@ impl Course {
         period: f64,
     ) {
         let most = self.args.acceleration * period;
-        let brakes = walls.allow(&self.place, safe) - self.velocity;
+        let brakes = walls.allow(&self.place, safe, period) - self.velocity;
         let brakes = clipped(brakes, most);
         // Both velocities are allowed, and so is all that is between them.
         let wanted = joints.slowed(wanted);
         let braked = self.velocity + brakes;
-        let more = walls.allow(&self.place, wanted) - braked;
+        let more = walls.allow(&self.place, wanted, period) - braked;
         let more = more * part_within(&brakes, &more, most);
         let change = brakes + joints.limited(&self.joints, &braked, &more, period);
         let before = self.velocity;

@@ -148,8 +148,8 @@ impl Ended {
             self.number("max_acceleration_ratio") <= 1.0 + 1e-6,
             "{told}"
         );
-        // 4 m/s^2 in 4.5 ms.
-        assert!(self.number("max_step_m_s") <= 4.0 * 0.0045 + 1e-6, "{told}");
+        // 6 m/s^2 in 4.5 ms.
+        assert!(self.number("max_step_m_s") <= 6.0 * 0.0045 + 1e-6, "{told}");
         assert_eq!(self.result["unread"], 0, "{told}");
     }
 

@@ -348,8 +348,8 @@ fn balls_are_followed_smoothly_at_any_latency_about_as_well_as_a_kalman_filter_c
             assert!(worse >= least, "{told}: {worse}");
             // What no hand could do says how much that is; the joints of an arm allow some 3 m/s^2 outwards.
             if ball == Ball::Saccade {
-                let bounds = [4.0, 3.0].map(|hand| jumps::least_rms(hand, latency[0]));
-                for (hand, bound) in ["4", "3"].iter().zip(bounds) {
+                let bounds = [6.0, 3.0].map(|hand| jumps::least_rms(hand, latency[0]));
+                for (hand, bound) in ["6", "3"].iter().zip(bounds) {
                     let most = without.rms() / bound;
                     println!(
                         "{told}: no hand of {hand} m/s^2 comes below {:.1} mm, {most:.2} times",
