@@ -223,10 +223,12 @@ impl Looking {
                     }
                 }
                 Err(error) => {
-                    let error = error.to_string();
-                    if failing.as_ref() != Some(&error) {
+                    // What was measured of a picture is another number each time, and no news.
+                    let mut kind = error.to_string();
+                    kind.retain(|letter| !letter.is_ascii_digit());
+                    if failing.as_ref() != Some(&kind) {
                         tracing::warn!(camera = self.args.camera, "no picture: {error}");
-                        failing = Some(error);
+                        failing = Some(kind);
                     }
                 }
             }
