@@ -84,6 +84,8 @@ pub struct Shown {
     /// When something was changed last, s, and how many changes are still on their way.
     changed: f64,
     changing: u32,
+    /// Where stacks stood in the table's frame when the table was taken or read last.
+    stood: Vec<[f64; 2]>,
     /// Until when a speck hides a square, s.
     speck: Option<(f64, u8)>,
     pub looks: Looks,
@@ -142,6 +144,7 @@ impl Shown {
             bodies: bodies.collect(),
             changed: f64::INFINITY,
             changing: 0,
+            stood: Vec::new(),
             speck: None,
             looks: Looks::default(),
             lit: 1.0,
@@ -160,14 +163,10 @@ impl Shown {
         let lies = table.board.yaw + quarter(&table.board);
         let board = at(table.board.at, TABLE_M + 0.5 * BOARD_M, lies);
         self.put(BOARD, board, &mut moved);
-        // What stands on a board that is moved goes with it.
-        let near = match self.args.real && moved.is_empty() {
-            true => SAME_M,
-            false => 1e-6,
-        };
         for hue in [Hue::Light, Hue::Dark] {
-            self.take_discs(table, hue, near, &mut moved);
+            self.take_discs(table, hue, &mut moved);
         }
+        self.stood = stood(table);
         self.put(HAND, hand(table), &mut moved);
         self.put(SPECK, self.speck_at(&table.board), &mut moved);
         if !moved.is_empty() {
@@ -192,27 +191,39 @@ impl Shown {
     }
 
     /// A disc that is so near to where one is to be, m, stays.
-    fn take_discs(&mut self, table: &Table, hue: Hue, near: f64, moved: &mut Vec<usize>) {
+    /// Which of these bodies is the nearest to a pose, by its place among them, and how far it is, m.
+    fn nearest(&self, free: &[usize], pose: &Isometry3<f64>) -> Option<(usize, f64)> {
+        let far = |nth: &usize| {
+            let body = self.bodies.get(*nth);
+            body.map_or(f64::INFINITY, |body| {
+                (body.pose.translation.vector - pose.translation.vector).norm()
+            })
+        };
+        let all = free.iter().map(far).enumerate();
+        all.min_by(|one, other| one.1.total_cmp(&other.1))
+    }
+
+    fn take_discs(&mut self, table: &Table, hue: Hue, moved: &mut Vec<usize>) {
         let first = FIRST + DISCS * usize::from(hue == Hue::Dark);
         let mut free: Vec<usize> = (first..first + DISCS).collect();
         let mut missing = Vec::new();
         for pose in places(table, hue, self.args.disc_m) {
-            let far = |nth: &usize| {
-                let body = self.bodies.get(*nth);
-                body.map_or(f64::INFINITY, |body| {
-                    (body.pose.translation.vector - pose.translation.vector).norm()
-                })
+            let at = [pose.translation.x, pose.translation.y];
+            let untouched = self.stood.iter().any(|stood| apart(*stood, at) < 1e-6);
+            let near = match self.args.real && untouched {
+                true => SAME_M,
+                false => 1e-6,
             };
             // The nearest: in a stack others are about as near.
-            let nearest = (0..free.len()).map(|place| (place, far(&free[place])));
-            match nearest.min_by(|one, other| one.1.total_cmp(&other.1)) {
+            match self.nearest(&free, &pose) {
                 // It stands as it stands.
                 Some((place, off)) if off < near => drop(free.swap_remove(place)),
                 _ => missing.push(pose),
             }
         }
         for pose in missing {
-            if let Some(nth) = free.pop() {
+            if let Some((place, _)) = self.nearest(&free, &pose) {
+                let nth = free.swap_remove(place);
                 self.put(nth, pose, moved);
             }
         }
@@ -299,6 +310,7 @@ impl Shown {
                 }),
             }
         }
+        self.stood = stood(table);
         self.changed = now;
     }
 
@@ -356,6 +368,12 @@ fn hand(table: &Table) -> Isometry3<f64> {
         true => at(hand_at(table), TABLE_M + BOARD_M + z, table.board.yaw),
         false => hidden(HAND),
     }
+}
+
+/// Where stacks stand in the table's frame, m.
+fn stood(table: &Table) -> Vec<[f64; 2]> {
+    let stacks = table.stacks.iter();
+    stacks.map(|stack| table_at(stack, &table.board)).collect()
 }
 
 /// Where the discs of a colour are to be.

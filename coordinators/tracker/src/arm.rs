@@ -3,7 +3,7 @@
 //! The hand keeps how it is turned. Where the wrist is nearly straight, joints 4 and 6 could keep that only by turning against each other
 //! at any speed. There it gives way: the place is kept, and the turn follows as far as it costs little, by damped least squares
 //! (S. Chiaverini, B. Siciliano and O. Egeland, IEEE Trans. Control Systems Technology 2(2), 1994). So the hand passes a
-//! singularity of its wrist. It stays before those of shoulder and elbow, behind which the arm has no posture.
+//! singularity of its wrist. It stays before those of shoulder and elbow: behind them the arm has no posture, or one without a way back.
 
 use mcs::{
     Joints,

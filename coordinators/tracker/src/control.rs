@@ -25,9 +25,14 @@ const BRAKES: f64 = 0.3;
 /// How fast force and mouse move a hand that has no target: parts of their displacement for each second.
 const FREELY: f64 = 2.0;
 
-/// The hand stays so far before the end of what the arm reaches, m, and finds that end by so many halvings of the way there.
+/// The hand stays so far before the end of what the arm reaches, m. It looks for that end in steps as long, in so many at most, and finds
+/// it by so many halvings of one.
 const SHORT: f64 = 0.02;
-const HALVINGS: u32 = 10;
+const MOST_STEPS: f64 = 16.0;
+const HALVINGS: u32 = 7;
+
+/// A hand that is held is let go so many times farther from the end.
+const HELD: f64 = 1.25;
 
 /// How the hand follows.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
@@ -389,25 +394,37 @@ impl Control {
         let from = self.course.place;
         let way = goal + brakes - from;
         let ahead = way.try_normalize(0.0).unwrap_or_else(Vector3::zeros);
-        // And where one does that brakes now: behind a singularity on the way there may be reach again, in a posture without a way back.
-        let speed = self.course.velocity.dot(&ahead).max(0.0);
-        let now = ahead * (0.5 * speed * speed / self.braking(joints, &ahead));
-        let further = ahead * SHORT;
-        let mut is_short = |way: &Vector3<f64>| limits_at(&(from + way + further)).is_none();
-        let Some(way) = [now, way].into_iter().find(|way| is_short(way)) else {
+        // A hand that is held stays so until it is a little farther from the end: noise does not let it go.
+        let short = SHORT * if self.beyond.is_some() { HELD } else { 1.0 };
+        let mut ends = |way: &Vector3<f64>, on: &Vector3<f64>| {
+            let end = from + way + on * short;
+            limits_at(&end).is_none().then_some(end)
+        };
+        // Behind a singularity there may be reach again, in a posture without a way back. So all of the way counts, and all of that on
+        // which the hand comes to rest if it brakes now, as hard as it does when it is held.
+        let velocity = self.course.velocity;
+        let stop = velocity * (0.5 * velocity.norm() / self.args.course.acceleration);
+        let on = velocity.try_normalize(AT_REST).unwrap_or(ahead);
+        let of_stop = parts(&stop).find_map(|part| ends(&(stop * part), &on));
+        let first = parts(&way).find_map(|part| Some((part, ends(&(way * part), &ahead)?)));
+        let Some(end) = of_stop.or(first.map(|(_, end)| end)) else {
             self.beyond = None;
             return (goal, moving);
         };
-        if self.beyond.replace(from + way + further).is_none() {
+        if self.beyond.replace(end).is_none() {
             self.counts.held += 1;
         }
-        let (mut good, mut part) = (0.0, 0.5);
-        for halving in 2..=HALVINGS + 1 {
-            if !is_short(&(way * part)) {
-                good = part;
+        let (Some((part, _)), None) = (first, of_stop) else {
+            return (from, Vector3::zeros());
+        };
+        // The end is in the last of these steps.
+        let (mut good, mut bad) = ((part - 1.0 / steps(&way)).max(0.0), part);
+        for _ in 0..HALVINGS {
+            let middle = 0.5 * (good + bad);
+            match ends(&(way * middle), &ahead) {
+                Some(_) => bad = middle,
+                None => good = middle,
             }
-            let step = 0.5_f64.powi(halving as i32);
-            part = good + step;
         }
         (from + way * good, Vector3::zeros())
     }
@@ -450,6 +467,17 @@ impl Control {
     pub fn offset(&self) -> Vector3<f64> {
         self.offset
     }
+}
+
+/// In how many steps it is looked for an end on a way.
+fn steps(way: &Vector3<f64>) -> f64 {
+    (way.norm() / SHORT).ceil().clamp(1.0, MOST_STEPS)
+}
+
+/// The ends of these steps, as parts of the way.
+fn parts(way: &Vector3<f64>) -> impl Iterator<Item = f64> + use<> {
+    let steps = steps(way);
+    (1..=steps as u32).map(move |step| f64::from(step) / steps)
 }
 
 #[cfg(test)]
@@ -616,6 +644,52 @@ mod tests {
         assert!((0.12..0.15).contains(&furthest), "{furthest}");
         assert!(worst <= 1.0 + 1e-9 && last < 0.01, "{worst} {last}");
         assert!(control.counts().held >= 3, "{:?}", control.counts());
+    }
+
+    #[test]
+    fn whatever_the_ball_does_the_hand_does_not_pass_a_singularity_behind_which_the_arm_reaches_again()
+     {
+        // A wall of places without reach, 50 mm thick, and a ball that goes through it and back, or aside and then across.
+        let ways: [fn(f64) -> [f64; 2]; 3] = [
+            |t| [0.45 * (1.2 * t).sin(), 0.0],
+            |t| {
+                [
+                    0.12 + 0.4 * (0.5 * t).sin().max(0.0),
+                    0.25 * (3.0 * t).sin(),
+                ]
+            },
+            |t| {
+                [
+                    if t % 4.0 < 2.0 { 0.05 } else { 0.5 },
+                    0.2 * (t % 4.0) - 0.4,
+                ]
+            },
+        ];
+        for (nth, way) in ways.into_iter().enumerate() {
+            let mut control = Control::new(ControlArgs::default(), Point3::origin());
+            let ball = |t: f64| {
+                let [x, y] = way(t);
+                Point3::new(x, y, 0.0)
+            };
+            let (mut worst, mut furthest): (f64, f64) = (0.0, 0.0);
+            for tick in 1..4000_u32 {
+                let now = f64::from(tick) * PERIOD;
+                let seen = now - 0.04;
+                if tick.is_multiple_of(9) {
+                    control.measure(now, seen, &ball(seen));
+                }
+                let reached = |place: &Point3<f64>| !(0.15..0.2).contains(&place.x);
+                let limits = |place: &Point3<f64>| reached(place).then_some(JointLimits::NONE);
+                let none = JointLimits::NONE;
+                worst = worst.max(control.go_within(now, [&NONE, &NONE], PERIOD, &none, limits));
+                furthest = furthest.max(control.course().place.x);
+            }
+            assert!((0.11..0.15).contains(&furthest), "{nth}: {furthest}");
+            assert!(worst <= 1.0 + 1e-9, "{nth}: {worst}");
+            // It is held for each time that the ball goes there, and not again and again.
+            let held = control.counts().held;
+            assert!((2..=12).contains(&held), "{nth}: {held}");
+        }
     }
 
     #[test]

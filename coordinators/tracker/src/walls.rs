@@ -218,11 +218,10 @@ mod tests {
                     prop_assert!(course.ratio(&before, PERIOD) <= 1.0 + 1e-9);
                     for wall in &list {
                         let (from, to) = (off(wall, &there), off(wall, &course.place));
-                        // One step of braking is what the place before this one did not know of.
                         let step = BRAKES * args.acceleration * PERIOD;
                         if from > 0.0 && to <= 0.0 {
                             let fast = (from - to) / PERIOD;
-                            prop_assert!(fast <= wall.contact_m_s + 2.0 * step, "{fast} m/s");
+                            prop_assert!(fast <= wall.contact_m_s + 0.5 * step, "{fast} m/s");
                         }
                     }
                 }
