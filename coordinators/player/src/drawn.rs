@@ -8,7 +8,7 @@ use scene::{Part, Pose, Said, Seen, Solid, Source, View};
 use crate::{
     room::Inner,
     shown::FLOOR_M,
-    wire::{BOARD_M, DISC_M, FIELD_M, TABLE_M, centre},
+    wire::{BOARD_M, FIELD_M, TABLE_M, centre},
 };
 
 /// The table: its middle, and half its edges, m.
@@ -116,7 +116,7 @@ fn view(inner: &Inner) -> View {
     };
     let disc = Solid::Cylinder {
         pose: Pose::default(),
-        half: 0.5 * DISC_M,
+        half: 0.5 * inner.disc_m(),
         radius: DISC,
     };
     let mut parts = vec![part("table", "furniture", vec![block(TABLE[1])], GREY)];
@@ -151,7 +151,7 @@ fn view(inner: &Inner) -> View {
         };
         let spot = Solid::Cylinder {
             pose: Pose::default(),
-            half: 0.5 * DISC_M + 0.008,
+            half: 0.5 * inner.disc_m() + 0.008,
             radius: 0.024,
         };
         parts.push(part(

@@ -26,7 +26,7 @@ use self::{
     ahead::{At, Kept, Then, here},
     sight::Lesson,
 };
-use crate::wire::{DISC_M, Errand, Hindrance, Spot, TABLE_M};
+use crate::wire::{self, Errand, Hindrance, Spot, TABLE_M, disc_m};
 
 /// The middle of the pads is so far above the lower side of the lowest disc that they hold, m.
 const PADS_M: f64 = 0.016;
@@ -39,6 +39,7 @@ const EARLY_M: f64 = 0.006;
 /// Turns of the gripper about the vertical: the first with which the arm gets there, in parts of the turn after which its fingers
 /// stand as before.
 const TURNS: [f64; 4] = [0.0, 0.5, 0.25, -0.25];
+const MOST_FINGERS: u8 = 6;
 /// Diameter of a disc, and by how much what is held may differ, m.
 const DISC_WIDTH_M: f64 = 0.04;
 const TOLERANCE_M: f64 = 0.004;
@@ -127,10 +128,6 @@ const fn fingers() -> u8 {
     2
 }
 
-pub(crate) const fn disc_m() -> f64 {
-    DISC_M
-}
-
 const fn speed() -> f64 {
     0.6
 }
@@ -165,7 +162,7 @@ impl Stand {
         let [under_from, under_to] = errand.beneath();
         let stand = |at, spot: Spot, below: u8| {
             let floor = match spot {
-                Spot::Board(_) => TABLE_M + crate::wire::BOARD_M,
+                Spot::Board(_) => TABLE_M + wire::BOARD_M,
                 _ => TABLE_M,
             };
             Self {
@@ -224,18 +221,13 @@ impl ArmArgs {
         };
         keys.check(task, app, "checkers::player::args", findings);
         coordinators::need_task(task, app, "real.paths", &self.paths, findings);
-        let mut wrong = |key: &str, text: String| {
-            let place = task.args.locate(key).unwrap_or_else(|| task.place.clone());
-            findings.push(Finding::error("checkers::player::args", text).at(place));
-        };
-        if self.fingers < 2 {
-            let text = format!("`real.fingers` is {}, and two grasp at least", self.fingers);
-            wrong("real.fingers", text);
-        }
-        // Two of them, a king, are between pads and palm.
-        if !(self.disc_m > 0.0 && self.disc_m <= 0.02) {
-            let text = format!("`real.disc_m` is {}; 0.02 m is the most", self.disc_m);
-            wrong("real.disc_m", text);
+        wire::check_disc_m(task, "real.disc_m", self.disc_m, findings);
+        if !(2..=MOST_FINGERS).contains(&self.fingers) {
+            let place = task.args.locate("real.fingers");
+            let text = format!("`real.fingers` is {}", self.fingers);
+            let finding = Finding::error("checkers::player::args", text);
+            let finding = finding.at(place.unwrap_or_else(|| task.place.clone()));
+            findings.push(finding.help(format!("give from 2 to {MOST_FINGERS}")));
         }
         self.gripper.check(task, app, findings);
         if let Some(wrist) = &self.wrist {

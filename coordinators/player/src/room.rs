@@ -26,8 +26,7 @@ use crate::{
     shown::{Shown, ShownArgs, is_disc},
     table::{Chances, Table},
     wire::{
-        self, Close, DISC_M, DragDisc, FIELD_M, Go, Hear, Hue, Looked, Open, See, Shine, Shove,
-        Truth, Why,
+        self, Close, DragDisc, FIELD_M, Go, Hear, Hue, Looked, Open, See, Shine, Shove, Truth, Why,
     },
 };
 
@@ -127,6 +126,7 @@ pub(crate) fn register(registry: &mut Registry) {
             coordinators::need_task(task, app, "player", &args.player, findings);
             if let Some(shown) = &args.shown {
                 coordinators::need_task(task, app, "shown.world", &shown.world, findings);
+                wire::check_disc_m(task, "shown.disc_m", shown.disc_m, findings);
                 if shown.real {
                     coordinators::need_task(task, app, "shown.mcs", &shown.mcs, findings);
                 }
@@ -224,7 +224,11 @@ impl Room {
         }
         let inner = Inner {
             table,
-            drawn: Shown::for_people(),
+            drawn: Shown::for_people(
+                args.shown
+                    .as_ref()
+                    .map_or_else(wire::disc_m, |shown| shown.disc_m),
+            ),
             guest,
             person,
             heard: 0,
@@ -451,15 +455,15 @@ impl Inner {
 
     /// How high a disc is, m.
     pub fn disc_m(&self) -> f64 {
-        let shown = self.shown.as_ref();
-        shown.map_or(DISC_M, |shown| shown.args.disc_m)
+        self.drawn.args.disc_m
     }
 
     /// Counts what presses on the arm besides the links that hold discs.
     pub fn note(&mut self, touches: impl Iterator<Item = Touch>) {
         let holds = |link: &str| {
+            let link = link.rsplit('.').next().unwrap_or(link);
             let mut holding = self.shown.iter().flat_map(|shown| &shown.args.holding);
-            holding.any(|own| link.contains(own.as_str()))
+            holding.any(|own| !own.is_empty() && link.starts_with(own.as_str()))
         };
         for Touch { link, force_n } in touches.filter(|touch| !holds(&touch.link)) {
             let pressed = &mut self.table.truth.pressed;

@@ -8,9 +8,8 @@ use nalgebra::{Isometry3, Matrix4, Translation3, UnitQuaternion, Vector3};
 use serde::Deserialize;
 
 use crate::{
-    real::disc_m,
     table::{Stack, Table, table_at},
-    wire::{BOARD_M, Hue, Looked, Looks, Pose, SURE, TABLE_M, apart, centre},
+    wire::{BOARD_M, Hue, Looked, Looks, Pose, SURE, TABLE_M, apart, centre, disc_m},
 };
 
 /// Arguments.
@@ -27,7 +26,7 @@ pub struct ShownArgs {
     /// How high a disc is, m.
     #[serde(default = "disc_m")]
     pub disc_m: f64,
-    /// Which links of a real hand hold discs, by parts of their names: what presses on others makes a game untrue.
+    /// Which links of a real hand hold discs, by the beginnings of their names: what presses on others makes a game untrue.
     #[serde(default = "holding")]
     pub holding: Vec<String>,
     /// The client interface of a real arm: somebody may stop it, and switch it on.
@@ -115,14 +114,14 @@ const SPECK: usize = 2;
 const FIRST: usize = 3;
 
 impl Shown {
-    /// A table that people look at, and no camera.
+    /// A table that people look at, and no camera, with discs so high, m.
     #[must_use]
-    pub fn for_people() -> Self {
+    pub fn for_people(disc_m: f64) -> Self {
         Self::new(ShownArgs {
             world: String::new(),
             eye: [0.0; 3],
             real: false,
-            disc_m: disc_m(),
+            disc_m,
             holding: holding(),
             mcs: mcs(),
         })
@@ -190,7 +189,6 @@ impl Shown {
         }
     }
 
-    /// A disc that is so near to where one is to be, m, stays.
     /// Which of these bodies is the nearest to a pose, by its place among them, and how far it is, m.
     fn nearest(&self, free: &[usize], pose: &Isometry3<f64>) -> Option<(usize, f64)> {
         let far = |nth: &usize| {
@@ -203,6 +201,7 @@ impl Shown {
         all.min_by(|one, other| one.1.total_cmp(&other.1))
     }
 
+    /// What nobody touched stays as it stands.
     fn take_discs(&mut self, table: &Table, hue: Hue, moved: &mut Vec<usize>) {
         let first = FIRST + DISCS * usize::from(hue == Hue::Dark);
         let mut free: Vec<usize> = (first..first + DISCS).collect();

@@ -9,16 +9,35 @@ use coordinators::{
     dom::DomStore,
     outcome::{Failure, Outcome},
 };
-use ctos::task::{Context, HandlerError};
+use ctos::{
+    config::TaskConfig,
+    diagnostic::{Finding, Findings},
+    task::{Context, HandlerError},
+};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 /// Side of a field, m.
 pub const FIELD_M: f64 = 0.06;
 
-/// How high the table is, the board on it, and a disc, m.
+/// How high the table is, and the board on it, m.
 pub const TABLE_M: f64 = 0.4;
 pub const BOARD_M: f64 = 0.02;
-pub const DISC_M: f64 = 0.01;
+
+/// How high a disc is when nothing else is said, and at most: two of them, a king, are held below a palm, m.
+pub const fn disc_m() -> f64 {
+    0.01
+}
+const HIGHEST_M: f64 = 0.02;
+
+/// A finding when a disc of `task`'s arguments is not as high as one may be.
+pub fn check_disc_m(task: &TaskConfig, key: &str, disc_m: f64, findings: &mut Findings) {
+    if !(0.002..=HIGHEST_M).contains(&disc_m) {
+        let place = task.args.locate(key).unwrap_or_else(|| task.place.clone());
+        let text = format!("`{key}` is {disc_m}");
+        let finding = Finding::error("checkers::player::args", text).at(place);
+        findings.push(finding.help("give from 0.002 to 0.02 m, as the cell has it"));
+    }
+}
 
 /// The colour of a disc.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

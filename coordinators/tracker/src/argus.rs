@@ -225,7 +225,7 @@ impl Looking {
                 Err(error) => {
                     // What was measured of a picture is another number each time, and no news.
                     let mut kind = error.to_string();
-                    kind.retain(|letter| !letter.is_ascii_digit());
+                    kind.retain(char::is_alphabetic);
                     if failing.as_ref() != Some(&kind) {
                         tracing::warn!(camera = self.args.camera, "no picture: {error}");
                         failing = Some(kind);

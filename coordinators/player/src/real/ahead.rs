@@ -105,19 +105,19 @@ impl Kept {
     }
 }
 
-/// Poses down at a place, each with the index of its turn, in the order in which they are tried. After a turn by `period_deg` the
-/// fingers stand as before: of these poses the nearest to how the gripper is turned now comes first.
+/// Poses down at a place, each with the index of its turn, in the order in which they are tried. Turned by a part of
+/// the circle they stand as before: of these poses the nearest to how the gripper is turned now comes first.
 pub fn turned(
     stand: Stand,
     turns: &[f64],
-    period_deg: f64,
+    fingers: u8,
     now: &UnitQuaternion<f64>,
 ) -> Vec<(usize, Isometry3<f64>)> {
     let far = |pose: &Isometry3<f64>| pose.rotation.angle_to(now);
     let of_turn = |(nth, turn_deg): (usize, &f64)| {
-        let periods = std::iter::successors(Some(0.0), |turn| Some(turn + period_deg));
-        let same = periods.take_while(|turn| *turn < 360.0);
-        let mut same: Vec<_> = same.map(|turn| stand.pose(turn_deg + turn)).collect();
+        let part = 360.0 / f64::from(fingers);
+        let turns = (0..fingers).map(|nth| turn_deg + part * f64::from(nth));
+        let mut same: Vec<_> = turns.map(|turn| stand.pose(turn)).collect();
         same.sort_by(|one, other| far(one).total_cmp(&far(other)));
         same.into_iter().map(move |pose| (nth, pose))
     };
@@ -250,7 +250,7 @@ impl ArmArgs {
                 stand,
             })
         };
-        turned(stand, turns, self.period_deg(), &now)
+        turned(stand, turns, self.fingers, &now)
             .into_iter()
             .flat_map(|(turn, down)| way(turn, down))
             .collect()

@@ -200,13 +200,14 @@ fn wherever_the_board_lies_each_square_has_a_way_that_is_clear_of_everything_or_
 }
 
 #[test]
-fn open_fingers_are_clear_of_neighbours_of_squares_heaps_and_spare_discs_however_they_are_turned() {
+fn open_fingertips_are_clear_of_neighbours_of_squares_heaps_and_spare_discs_however_they_are_turned()
+ {
     for (app, [thick, wide]) in HANDS {
         // A disc has a radius of 20 mm.
         let open_m = Around::of(app, Vec::new()).real.gripper.open_m;
         let fingers = (0.5 * open_m + thick).hypot(0.5 * wide);
-        let mut all: Vec<[f64; 2]> = heaps(DISC_M).iter().map(|(_, stand)| stand.at).collect();
-        all.extend(squares(&MIDDLE, DISC_M).iter().map(|(_, stand)| stand.at));
+        let mut all: Vec<[f64; 2]> = heaps(disc_m()).iter().map(|(_, stand)| stand.at).collect();
+        all.extend(squares(&MIDDLE, disc_m()).iter().map(|(_, stand)| stand.at));
         for one in &all {
             for other in &all {
                 let off = crate::wire::apart(*one, *other);
@@ -214,6 +215,56 @@ fn open_fingers_are_clear_of_neighbours_of_squares_heaps_and_spare_discs_however
                 let is_clear = is_the_same || off > fingers + 0.02;
                 assert!(is_clear, "{app}: {one:?} {other:?}");
             }
+        }
+    }
+}
+
+#[test]
+fn in_the_first_turn_no_finger_is_over_a_king_that_was_put_on_the_tray_before() {
+    // So far out and so wide the last link of a finger is at the height of a king's top.
+    let [out, half] = [0.0583, 0.009];
+    for hue in [Hue::Light, Hue::Dark] {
+        let at = |place: u8| Spot::Tray(hue, place).on_table(&MIDDLE);
+        for place in 0..12 {
+            let [x, y] = at(place);
+            let links = [0.0_f64, 120.0, 240.0].map(|turn| {
+                let (sin, cos) = turn.to_radians().sin_cos();
+                [x + out * cos, y + out * sin]
+            });
+            for before in (0..place).map(at) {
+                let near = links.map(|link| crate::wire::apart(link, before));
+                assert!(
+                    near.iter().all(|near| *near > 0.02 + half),
+                    "{place} {near:?}"
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn room_robot_and_cell_of_an_app_have_discs_of_one_height() {
+    let configs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs");
+    for (name, _) in HANDS {
+        let app = config::load(&configs.join(name), &[], &[("vss", &VssExpander)]).unwrap();
+        let args = |task: &str, key: &str| app.task(task).unwrap().args.get(key).unwrap().clone();
+        let shown: crate::shown::ShownArgs = args("room", "shown").parse().unwrap();
+        let real: ArmArgs = args("robot", "real").parse().unwrap();
+        let cell: String = args("world", "cell").parse().unwrap();
+        let cell = Cell::read(&configs.join(cell)).unwrap();
+        let discs = cell
+            .objects
+            .iter()
+            .filter(|object| crate::shown::is_disc(&object.name));
+        let heights: Vec<f64> = discs
+            .map(|disc| match disc.shape.solid {
+                sim::shapes::Solid::Cylinder { half, .. } => 2.0 * half,
+                other => panic!("{other:?}"),
+            })
+            .collect();
+        assert_eq!(heights.len(), 48, "{name}");
+        for height in heights.into_iter().chain([shown.disc_m]) {
+            assert!((height - real.disc_m).abs() < 1e-9, "{name}: {height}");
         }
     }
 }
@@ -232,7 +283,7 @@ fn turned_by_a_part_of_the_circle_that_brings_each_finger_to_another_it_is_the_s
         // Whatever the turn is now, no finger goes farther round than half way to the next.
         for now in 0..36 {
             let now = stand.pose(f64::from(now) * 10.0).rotation;
-            let ways = ahead::turned(stand, &turns, real.period_deg(), &now);
+            let ways = ahead::turned(stand, &turns, real.fingers, &now);
             assert_eq!(ways.len(), turns.len() * usize::from(real.fingers));
             for (nth, _) in turns.iter().enumerate() {
                 let mut same = ways.iter().filter(|(turn, _)| *turn == nth);

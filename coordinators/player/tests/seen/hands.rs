@@ -191,13 +191,17 @@ fn both_sides_are_crowned_with_spare_discs_and_kings_are_carried_and_capture() {
 }
 
 #[test]
-fn three_fingers_carry_single_discs_crown_a_man_and_carry_the_king_that_captures() {
+fn three_fingers_carry_single_discs_crown_men_of_both_sides_and_carry_the_king() {
     let folder = tempfile::tempdir().unwrap();
     let opponent = record_from(folder.path(), "W:W6,22:B11,27", 3);
     let game = game_of("checkers-fingers.toml", 1, &[&opponent], &[]);
     assert_eq!(game["plies"], 3);
+    // A move with its crown, the crown of the other side, and a move of the king.
+    assert_eq!(game["carry"][1], 4, "{game:#}");
     let said = game["said"].to_string();
-    assert!(!said.contains("lost"), "{said}");
+    for word in ["lost", "please", "cannot"] {
+        assert!(!said.contains(word), "{said}");
+    }
 }
 
 #[test]
