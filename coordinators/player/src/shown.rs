@@ -479,6 +479,34 @@ mod tests {
         );
     }
 
+    #[test]
+    fn what_a_person_puts_straight_by_a_few_mm_is_moved_and_what_nobody_touched_is_not() {
+        let (mut table, mut shown) = (table(), shown(true));
+        let at = table.on(20).unwrap();
+        table.stacks[at].discs.push(Hue::Light);
+        shown.take(&table, 0.0);
+        let mut bodies = told(&shown);
+        // A man stands 9 mm aside, and the upper disc of the king on 20 so on the lower one.
+        let mut aside = |square: u8, above: bool| {
+            let [x, y] = table.board.on_table(centre(square));
+            let body = bodies.iter_mut().find(|body| {
+                let [at_x, at_y, at_z] = [3, 7, 11].map(|at| body.world_t_body[at]);
+                is_disc(&body.name) && apart([at_x, at_y], [x, y]) < 1e-6 && (at_z > 0.43) == above
+            });
+            body.unwrap().world_t_body[3] += 0.009;
+        };
+        aside(21, false);
+        aside(20, true);
+        shown.read(&mut table, &bodies, 1.0);
+        assert!(shown.take(&table, 2.0).is_empty());
+        table.straighten(&[21]);
+        let moved = shown.take(&table, 3.0);
+        assert_eq!(moved.len(), 1);
+        let [x, y] = table.board.on_table(centre(21));
+        let (_, pose) = shown.body(moved[0]).unwrap();
+        assert!((pose.translation.vector - Vector3::new(x, y, 0.425)).norm() < 1e-9);
+    }
+
     /// A table as it is, read surely; no hand is seen.
     fn read_of(table: &Table) -> Situation {
         let reading = |square: u8| {
