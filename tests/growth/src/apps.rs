@@ -465,7 +465,7 @@ pub fn names(size: u64) -> Result<Cost, Failed> {
 fn pair(size: u64, work: &str, sets: &[String]) -> Result<App, Failed> {
     let queue = size.clamp(64, 65_536);
     let text = format!(
-        "[app]\nuntil = \"last\"\nphase_timeout_s = 1000000\n[chassis.a]\n[task.t0]\nhandler = \"idle\"\non = \"a\"\nqueue = {queue}\n\
+        "[app]\nuntil = \"last\"\nphase_timeout_s = 3600\n[chassis.a]\n[task.t0]\nhandler = \"idle\"\non = \"a\"\nqueue = {queue}\n\
          [task.last]\nhandler = \"last\"\non = \"a\"\nargs = {{ work = \"{work}\", size = {size} }}\n"
     );
     loaded(&text, sets)
