@@ -113,6 +113,10 @@ fn balls_of_many_seeds_are_followed_smoothly_through_loss_and_return() {
                 assert!(ratios[0] > 2.0, "{ball:?} {latency}: {ratios:?}");
                 assert!(hidden.iter().all(|run| run.number("expired") >= 2.0));
             }
+            // Jumps that are seen later cannot be followed so well (docs/tracker.md, "Jumps").
+            if ball == BALLS[2] && latency == LATENCIES[0] {
+                assert!(ratios[0] > 1.9, "{ratios:?}");
+            }
             for run in on.iter().chain(&hidden) {
                 assert_eq!(run.result["stops"], 0, "{ball:?} {latency}: {}", run.result);
             }
